@@ -17,63 +17,43 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from numba import int32, njit, prange, uint32, uint64
+from numba import njit, prange
 
 from gsfusion_nb.geometry import se3
 from gsfusion_nb.tsdf.block_pool import BLOCK_VOXELS, VOXELS_PER_BLOCK
 from gsfusion_nb.tsdf.integrate import fuse_frame_ as reference
 from gsfusion_nb.tsdf.volume import TsdfVolume
-from gsfusion_nb.tsdf.voxel_update import (
-    INT16_ONE,
-    LEAST_COLOUR_WEIGHT,
-    LITTLE_COLOUR,
-    NEAREST_COLOUR_M,
-)
 from gsfusion_nb.types import Frame
 
 from ..runtime.numba.blocks import blocks_in_view
 from ..runtime.numba.launch import launching
 from ..runtime.numba.simd import (
-    absolute,
     any_lane,
-    byte_triples,
     count_lanes,
-    first_byte,
-    float_bits,
-    gather,
     gather_pairs,
     load,
-    maximum,
-    minimum,
     prefetch,
-    second_byte,
     select,
     splat,
     splat_int,
     sqrt,
-    store,
-    store_pairs,
-    third_byte,
     times,
     truncate,
 )
+from .averages import (
+    AVERAGES,
+    average_bytes,
+    average_floats,
+    colour_weight_of,
+    update,
+    update_colour_weight,
+)
+from .observable import MISSING, find_observable, packed_image
 
 f32 = np.float32
 _EPS = f32(1e-4)
 _ZERO = f32(0.0)
 _ONE = f32(1.0)
-_INFINITE = f32(np.inf)
-_GREY_LEVELS = f32(255.0)
-_LEAST = f32(LEAST_COLOUR_WEIGHT)
-_LITTLE = f32(LITTLE_COLOUR)
-_MOST_BY_DISTANCE = f32(NEAREST_COLOUR_M**-2)
-_MEAN, _EQ9, _INT16 = range(3)
-_AVERAGES = {"mean": _MEAN, "eq9": _EQ9, "int16": _INT16}
-_INT16_ONE = f32(INT16_ONE)
-_INT16_ULP = f32(1.0 / INT16_ONE)
-_ULP_IS_ONE = f32(2.0**23)
-"""From here on float32 numbers are whole: adding and subtracting it rounds a smaller positive
-number."""
 
 _CHUNK = 16
 """Blocks of one parallel task."""
@@ -104,191 +84,6 @@ class Voxels(NamedTuple):
     W: np.ndarray
     rgb: np.ndarray
     W_rgb: np.ndarray
-
-
-MISSING = f32(-1e9)
-"""Unknown depth."""
-
-_TILE = 8
-"""Edge of the finest tiles, pixels."""
-
-_SCAN = 4
-"""A box is looked up on the level of the pyramid where it is less than this many tiles wide."""
-
-_FIRST, _ROWS, _COLUMNS = range(3)
-"""Columns of a pyramid's table of levels: place of the first number, rows, columns."""
-
-
-class DepthPyramid(NamedTuple):
-    """Largest depth of tiles of 8, 16, 32 ... pixels, level after level in one array."""
-
-    largest: np.ndarray
-    levels: np.ndarray
-    """[L, 3]: see ``_FIRST``."""
-
-
-def packed_image(
-    depth: np.ndarray, colour: np.ndarray, near_m: float
-) -> tuple[np.ndarray, DepthPyramid]:
-    """Depth bits and, if ``colour`` [H W 3] has any bytes, colour of every pixel in one word; a
-    pyramid of depths.
-
-    Unknown depth becomes ``MISSING``.
-    """
-    height, width = depth.shape
-    levels = [(0, -(-height // _TILE), -(-width // _TILE))]
-    while levels[-1][_ROWS] > 1 or levels[-1][_COLUMNS] > 1:
-        first, h, w = levels[-1]
-        levels.append((first + h * w, (h + 1) // 2, (w + 1) // 2))
-    pixels = np.empty(height * width, np.uint64)
-    pyramid = DepthPyramid(
-        largest=np.empty(levels[-1][_FIRST] + 1, np.float32), levels=np.array(levels)
-    )
-    _pack(depth, colour, f32(near_m), pyramid, pixels)
-    return pixels, pyramid
-
-
-@njit(parallel=True, cache=True, error_model="numpy")
-def _pack(depth, colour, near_m, pyramid, pixels):
-    """See ``packed_image``."""
-    largest = pyramid.largest
-    levels = pyramid.levels
-    height, width = depth.shape
-    h = levels[0, _ROWS]
-    w = levels[0, _COLUMNS]
-    flat_depth = depth.reshape(-1)
-    has_bytes = len(colour) > 0
-    for i in prange(h):
-        column = np.full(w * _TILE + 16, MISSING, np.float32)
-        missing = splat(MISSING)
-        zero = splat(_ZERO)
-        nearest = splat(near_m)
-        infinite = splat(_INFINITE)
-        for y in range(i * _TILE, min(height, i * _TILE + _TILE)):
-            for x in range(0, width - 15, 16):
-                at = y * width + x
-                d = load(flat_depth, at)
-                d = select((d > zero) & (d >= nearest) & (d < infinite), d, missing)
-                store(column, x, maximum(load(column, x), d))
-                store_pairs(
-                    pixels,
-                    at,
-                    d,
-                    byte_triples(colour, 3 * at) if has_bytes else splat_int(int32(0)),
-                )
-            for x in range(width - width % 16, width):
-                d = depth[y, x]
-                d = d if (d > _ZERO) & (d >= near_m) & (d < _INFINITE) else MISSING
-                column[x] = max(column[x], d)
-                at = y * width + x
-                word = uint32(0)
-                if has_bytes:
-                    for c in range(3):
-                        word |= uint32(colour[3 * at + c]) << uint32(8 * c)
-                pixels[at] = uint64(float_bits(d)) | uint64(word) << uint64(32)
-        for j in range(w):
-            most = MISSING
-            for x in range(j * _TILE, j * _TILE + _TILE):
-                most = max(most, column[x])
-            largest[i * w + j] = most
-    for k in range(1, levels.shape[0]):
-        first = levels[k - 1, _FIRST]
-        fine_h = levels[k - 1, _ROWS]
-        fine_w = levels[k - 1, _COLUMNS]
-        for i in range(levels[k, _ROWS]):
-            for j in range(levels[k, _COLUMNS]):
-                most = MISSING
-                for y in range(2 * i, min(2 * i + 2, fine_h)):
-                    for x in range(2 * j, min(2 * j + 2, fine_w)):
-                        most = max(most, largest[first + y * fine_w + x])
-                largest[levels[k, _FIRST] + i * levels[k, _COLUMNS] + j] = most
-
-
-@njit(cache=True, error_model="numpy")
-def farthest(largest, levels, box, width, height):
-    """Largest known depth in a box of pixels."""
-    low_u, high_u, low_v, high_v = box
-    u0 = int(max(low_u, 0.0))
-    u1 = int(min(high_u, width - 1.0))
-    v0 = int(max(low_v, 0.0))
-    v1 = int(min(high_v, height - 1.0))
-    level = 0
-    tile = _TILE
-    while (
-        level < levels.shape[0] - 1
-        and max(u1 // tile - u0 // tile, v1 // tile - v0 // tile) >= _SCAN
-    ):
-        level = level + 1
-        tile = tile * 2
-    first = levels[level, _FIRST]
-    columns = levels[level, _COLUMNS]
-    most = MISSING
-    for i in range(v0 // tile, v1 // tile + 1):
-        for j in range(u0 // tile, u1 // tile + 1):
-            most = max(most, largest[first + i * columns + j])
-    return most
-
-
-@njit(parallel=True, cache=True, error_model="numpy")
-def find_observable(coords, rows, M, axis_z, limits, size, pyramid):
-    """Those of the ``blocks_in_view`` with a voxel that may be observed: in the picture, not too
-    far, not hidden.
-
-    M [3, 4]: homogeneous pixel coordinates (U, V, Z) of a world point. axis_z: third row of T_CW.
-    """
-    in_view = np.zeros(len(rows), np.bool_)
-    height, width = size
-    far_m = limits.far
-    truncation = limits.truncation
-    largest = pyramid.largest
-    levels = pyramid.levels
-    side = BLOCK_VOXELS * limits.voxel_size
-    half_z = 0.5 * side * (abs(axis_z[0]) + abs(axis_z[1]) + abs(axis_z[2]))
-    for i in prange(len(rows)):
-        b = rows[i]
-        x = side * (coords[b, 0] + 0.5)
-        y = side * (coords[b, 1] + 0.5)
-        z = side * (coords[b, 2] + 0.5)
-        Z = M[2, 0] * x + M[2, 1] * y + M[2, 2] * z + M[2, 3]
-        if Z + half_z <= 0.0 or Z - half_z >= far_m + truncation:
-            continue
-        U = M[0, 0] * x + M[0, 1] * y + M[0, 2] * z + M[0, 3]
-        V = M[1, 0] * x + M[1, 1] * y + M[1, 2] * z + M[1, 3]
-        low_u = 0.0
-        low_v = 0.0
-        high_u = width + 1.0
-        high_v = height + 1.0
-        if Z - half_z > 0.01:
-            low_u, high_u, low_v, high_v = _box_around(M, (U, V, Z), side)
-            if high_u < 1.0 or high_v < 1.0 or low_u > width + 1 or low_v > height + 1:
-                continue
-        box = (low_u - 1.0, high_u - 1.0, low_v - 1.0, high_v - 1.0)
-        in_view[i] = (
-            Z - half_z < farthest(largest, levels, box, width, height) + truncation + 1e-5 * Z
-        )
-    return rows[in_view]
-
-
-@njit(cache=True, error_model="numpy")
-def _box_around(M, centre, side):
-    """Smallest and largest u, and v, of the corners of a block in front of the camera."""
-    U, V, Z = centre
-    low_u = 1e9
-    low_v = 1e9
-    high_u = -1e9
-    high_v = -1e9
-    for c in range(8):
-        a = 0.5 * side if c & 1 else -0.5 * side
-        b = 0.5 * side if c & 2 else -0.5 * side
-        d = 0.5 * side if c & 4 else -0.5 * side
-        inv_z = 1.0 / (Z + M[2, 0] * a + M[2, 1] * b + M[2, 2] * d)
-        u = (U + M[0, 0] * a + M[0, 1] * b + M[0, 2] * d) * inv_z
-        v = (V + M[1, 0] * a + M[1, 1] * b + M[1, 2] * d) * inv_z
-        low_u = min(low_u, u)
-        high_u = max(high_u, u)
-        low_v = min(low_v, v)
-        high_v = max(high_v, v)
-    return low_u, high_u, low_v, high_v
 
 
 def fuse_frame_(volume: TsdfVolume, frame: Frame) -> int:
@@ -322,7 +117,7 @@ def fuse_frame_(volume: TsdfVolume, frame: Frame) -> int:
     falling = config.colour_weights == "falling"
     method = (
         config.sdf == "ray",
-        _AVERAGES[config.average],
+        AVERAGES[config.average],
         config.weighs_colours,
         config.colour_by_distance,
         falling,
@@ -361,86 +156,6 @@ def _offsets(T_CW, K, voxel_size):
     return offsets
 
 
-@njit(cache=True, error_model="numpy")
-def _as_published(D, d, W, W_k, average):
-    """Averages "eq9" and "int16" of ``tsdf_update``."""
-    if average == _EQ9:
-        return (D * W + d * W_k) / (W + W_k)
-    unit = splat(_INT16_ONE)
-    one = splat(_ONE)
-    total = _rounded(D * unit) * (W_k - one) + _truncated(d * unit)
-    return _truncated(total / W_k) * splat(_INT16_ULP)
-
-
-@njit(cache=True, error_model="numpy")
-def _rounded(x):
-    """The whole numbers next to lanes of less than 2^22 in size."""
-    shift = splat(_ULP_IS_ONE * f32(1.5))
-    return (x + shift) - shift
-
-
-@njit(cache=True, error_model="numpy")
-def _truncated(x):
-    """Lanes of less than 2^22 in size, rounded towards zero."""
-    zero = splat(_ZERO)
-    one = splat(_ONE)
-    whole = _rounded(x)
-    whole = select((x > zero) & (whole > x), whole - one, whole)
-    return select((x < zero) & (whole < x), whole + one, whole)
-
-
-@njit(inline="always")
-def _average_bytes(C, at, step, colour):
-    """Move the colours of sixteen voxels by ``step`` towards 8-bit ones; ``at``: where those of the
-    block begin."""
-    grey_level = splat(_ONE / _GREY_LEVELS)
-    green_at = at + VOXELS_PER_BLOCK
-    blue_at = at + 2 * VOXELS_PER_BLOCK
-    store(C, at, load(C, at) + step * (first_byte(colour) * grey_level - load(C, at)))
-    store(
-        C,
-        green_at,
-        load(C, green_at) + step * (second_byte(colour) * grey_level - load(C, green_at)),
-    )
-    store(
-        C, blue_at, load(C, blue_at) + step * (third_byte(colour) * grey_level - load(C, blue_at))
-    )
-
-
-@njit(inline="always")
-def _average_floats(C, at, step, rgb, pixel, observed):
-    """The same towards the colours of pixels in a float32 image."""
-    zero = splat(_ZERO)
-    green_at = at + VOXELS_PER_BLOCK
-    blue_at = at + 2 * VOXELS_PER_BLOCK
-    red = pixel * splat_int(int32(3))
-    green = red + splat_int(int32(1))
-    blue = red + splat_int(int32(2))
-    store(C, at, load(C, at) + step * (gather(rgb, red, observed, zero) - load(C, at)))
-    store(
-        C,
-        green_at,
-        load(C, green_at) + step * (gather(rgb, green, observed, zero) - load(C, green_at)),
-    )
-    store(
-        C, blue_at, load(C, blue_at) + step * (gather(rgb, blue, observed, zero) - load(C, blue_at))
-    )
-
-
-@njit(inline="always")
-def _colour_weight(sdf, inv_z, W_rgb, inv_band, by_distance, falling):
-    """See ``gsfusion_nb.tsdf.integrate.colour_weight``; ``inv_band``: 0 for no band."""
-    w = splat(_ONE)
-    if by_distance:
-        w = minimum(inv_z * inv_z, splat(_MOST_BY_DISTANCE))
-    ramp = splat(_ONE) - absolute(sdf) * inv_band
-    share = maximum(ramp, splat(_ZERO))
-    if not falling:
-        share = select(ramp >= splat(_ZERO), splat(_ONE), splat(_ZERO))
-    w = w * share
-    return select(splat(_LITTLE) > W_rgb, maximum(w, splat(_LEAST)), w)
-
-
 @njit(inline="always")
 def _corner(coords, row, side, T_CW, K):
     """A block's corner in the camera frame, times K: (u z, v z, z), each in all lanes."""
@@ -474,35 +189,6 @@ def _place(corner, offset, o, end_u, end_v):
     v = times(corner[1] + load(offset, _V + o), inv_z)
     in_image = (u >= one) & (u < end_u) & (v >= one) & (v < end_v) & (depth >= splat(_EPS))
     return in_image, inv_z, depth, u, v
-
-
-@njit(inline="always")
-def _update(D, W, at, sdf, observed, inv_truncation, most, average):
-    """The running average of sixteen voxels, Eq. 7 to 9. Returns the share of the new value."""
-    zero = splat(_ZERO)
-    one = splat(_ONE)
-    W_old = load(W, at)
-    D_old = load(D, at)
-    W_new = select(observed, minimum(W_old + one, most), W_old)  # Eq. 8
-    step = select(observed, one / W_new, zero)
-    d = maximum(minimum(times(sdf, inv_truncation), one), zero - one)  # Eq. 7
-    store(W, at, W_new)
-    if average == _MEAN:
-        store(D, at, D_old + select(observed, step * (d - D_old), zero))
-    else:
-        store(D, at, select(observed, _as_published(D_old, d, W_old, W_new, average), D_old))
-    return step
-
-
-@njit(inline="always")
-def _update_colour_weight(W_rgb, at, w, most):
-    """Add the weights ``w`` to those of sixteen colours. Returns the share of the new colours."""
-    W_old = load(W_rgb, at)
-    W_new = minimum(W_old + w, most)
-    store(W_rgb, at, W_new)
-    return select(
-        w > splat(_ZERO), minimum(w / maximum(W_new, splat(_LEAST)), splat(_ONE)), splat(_ZERO)
-    )
 
 
 @njit(parallel=True, cache=True, error_model="numpy")
@@ -574,18 +260,20 @@ def _fuse(rows, voxels, image, size, view, limits, method, n_updated):
                     continue
                 count += count_lanes(observed)
                 at = row * VOXELS_PER_BLOCK + o
-                step = _update(D, W, at, sdf, observed, inv_truncation, most, average)
+                step = update(D, W, at, sdf, observed, inv_truncation, most, average)
                 if weighs_colours:
-                    w = _colour_weight(sdf, inv_z, load(W_rgb, at), inv_band, by_distance, falling)
+                    w = colour_weight_of(
+                        sdf, inv_z, load(W_rgb, at), inv_band, by_distance, falling
+                    )
                     w = select(observed, w, zero)
                     if not any_lane(w > zero):
                         continue
-                    step = _update_colour_weight(W_rgb, at, w, most)
+                    step = update_colour_weight(W_rgb, at, w, most)
                 for c in range(3):
                     prefetch(C, 3 * next_row + c * VOXELS_PER_BLOCK + o)
                 colour_at = row * 3 * VOXELS_PER_BLOCK + o
                 if rgb.shape[0] > 0:
-                    _average_floats(C, colour_at, step, rgb, pixel, observed)
+                    average_floats(C, colour_at, step, rgb, pixel, observed)
                 else:
-                    _average_bytes(C, colour_at, step, colour)
+                    average_bytes(C, colour_at, step, colour)
         n_updated[task] = count

@@ -23,10 +23,12 @@ from gsfusion_nb.types import Camera, GaussianParams, RenderOutput
 
 from ..binning.layout import check_pairs
 from ..binning.numba import depth_order, list_tiles, sort_pairs, tile_windows
+from ..composite.backward import composite_backward
 from ..composite.layout import PAIR_SUMS, TILE, Image, IndexImages, PairLists
-from ..composite.numba import composite_backward, composite_forward
+from ..composite.numba import composite_forward
+from ..project.gradients import gradients_of
 from ..project.layout import pack_camera
-from ..project.numba import gradients_of, project
+from ..project.numba import project
 from ..runtime.numba.launch import launching, scratch
 from .host import blank, screen_of
 

@@ -137,7 +137,7 @@ def test_published_averages_of_equal_distances(average):
     numbers."""
     from numba import njit
 
-    from gsfusion_nb.kernels.integrate.numba import _AVERAGES, _as_published
+    from gsfusion_nb.kernels.integrate.averages import AVERAGES, as_published
     from gsfusion_nb.kernels.runtime.numba.simd import load, store
 
     @njit
@@ -146,7 +146,7 @@ def test_published_averages_of_equal_distances(average):
             store(
                 out,
                 i,
-                _as_published(load(D, i), load(d, i), load(W, i), load(W_k, i), code),
+                as_published(load(D, i), load(d, i), load(W, i), load(W_k, i), code),
             )
 
     g = torch.Generator().manual_seed(0)
@@ -162,7 +162,7 @@ def test_published_averages_of_equal_distances(average):
         d.numpy(),
         W.numpy(),
         W_k.numpy(),
-        _AVERAGES[average],
+        AVERAGES[average],
         got.numpy(),
     )
     torch.testing.assert_close(got, expected, rtol=0, atol=5e-7)

@@ -113,7 +113,7 @@ def test_no_size_of_tile_loses_a_surface(tile_px, mapped, monkeypatch):
 def test_walls_beside_the_camera_do_not_make_rays_start_at_it(mapped):
     """Blocks that no ray can meet do not count: all rays start at the nearest block of their tile,
     or never."""
-    from gsfusion_nb.kernels.raycast.numba import NEAR_END, look_up
+    from gsfusion_nb.kernels.raycast.reach import NEAR_END, look_up
     from gsfusion_nb.kernels.runtime.arguments import lens_of
     from gsfusion_nb.kernels.runtime.numba.blocks import blocks_in_view
 
