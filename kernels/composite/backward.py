@@ -1,7 +1,7 @@
 """The gradient of ``composite_forward``, one tile at a time; equations and names as there."""
 
 # Intrinsics are called without their typing context, which pyright cannot follow:
-# pyright: reportCallIssue=false
+# pyright: reportCallIssue=false, reportGeneralTypeIssues=false
 
 import numpy as np
 from numba import njit, prange

@@ -1,6 +1,9 @@
 """What of the map a view can meet: depths between which each tile's rays do, and the voxels that
 they may look up."""
 
+# Intrinsics are called without their typing context, which pyright cannot follow:
+# pyright: reportCallIssue=false
+
 import math
 
 import numpy as np
