@@ -26,6 +26,8 @@ from ..errors import ArgumentError
 from ..files import atomic_file
 from ..geometry.spherical_harmonics import SH_C0
 from ..render import render_forward, render_vjp
+from ..render.constants import NEAR_PLANE_M
+from ..render.near_plane import near_plane_m
 from ..types import Frame, GaussianParams
 from .mapping_run import MappingRun
 from .poses_in_map import frames_in_map
@@ -40,7 +42,7 @@ SEEN = "seen_px"
 
 
 def extra_columns(
-    params: GaussianParams, frames: Iterable[Frame]
+    params: GaussianParams, frames: Iterable[Frame], near_m: float = NEAR_PLANE_M
 ) -> dict[str, Shaped[np.ndarray, "N *C"]]:
     """Columns of Gaussians from the further images of frames.
 
@@ -52,6 +54,7 @@ def extra_columns(
     Args:
         params: The map, whose Gaussians are blended as in ``render``. [N] rows
         frames: With their poses in the map. All must have the same further images.
+        near_m: Nearer Gaussians are not drawn, metres.
 
     Returns:
         Name -> column; empty if the frames have no further images.
@@ -72,7 +75,7 @@ def extra_columns(
             if not sums:
                 return {}
         planes = {name: one.planes(moved.extra[name]) for name, one in sums.items()}
-        _, record = render_forward(grey, moved.camera, moved.T_WC)
+        _, record = render_forward(grey, moved.camera, moved.T_WC, near_m=near_m)
         everywhere = moved.depth_m.new_ones(moved.depth_m.shape)
         weights = _weight_sums(record, itertools.chain([everywhere], *planes.values()))
         seen_px += next(weights)
@@ -101,7 +104,8 @@ def write_extra_columns(run: MappingRun, folder: Path) -> None:
         return
     params = run.mapper.parts.params_now()
     try:
-        columns: dict[str, Any] = extra_columns(params, itertools.chain([first], frames))
+        near_m = near_plane_m(run.mapper.config)
+        columns: dict[str, Any] = extra_columns(params, itertools.chain([first], frames), near_m)
     except (ArgumentError, KeyError) as e:
         run.warnings.note_ending(f"no {EXTRA_COLUMNS}: {e}")
         return

@@ -83,7 +83,7 @@ def page_map(
     if birth_frames is not None:
         values = torch.as_tensor(birth_frames).cpu()[rows]
         columns = splat_rows.columns_of(few, len(few), {"birth_frame": values})
-    places = places_of(few, camera, T_WC, up_W.cpu().float())
+    places = places_of(few, camera, T_WC, up_W.cpu().float(), near_m)
     start = places[place]
     layout = splat_rows.RowLayout(columns=len(columns), harmonics=1)
     records = splat_rows.pack_rows(few, splat_rows.value_table(columns, len(few)), layout)

@@ -12,6 +12,7 @@ from ..checks import check_pose
 from ..errors import ArgumentError
 from ..evaluation import expected_depth_m
 from ..render import render
+from ..render.constants import NEAR_PLANE_M
 from ..types import Camera, GaussianParams
 
 Vector = Float[Tensor, "3"] | Sequence[float | int]
@@ -140,6 +141,7 @@ def places_of(
     camera: Camera,
     T_WC: Float[Tensor, "4 4"] | None,
     up_W: Float[Tensor, "3"],
+    near_m: float = NEAR_PLANE_M,
 ) -> dict[str, Place]:
     """Where a viewer of a map can be put.
 
@@ -149,6 +151,7 @@ def places_of(
         T_WC: The pose "photo"; without one it is a view of the whole map from 35 degrees above. Its
             pivot is at the median depth of the view.
         up_W: The world's up direction.
+        near_m: Nearer Gaussians are not drawn, metres.
 
     Returns:
         "photo", where the viewer starts; "above", without the roof; and "inside", in the middle of
@@ -168,7 +171,7 @@ def places_of(
     else:
         check_pose("T_WC", T_WC)
         pose = T_WC.detach().cpu().float()
-        depth_m = expected_depth_m(render(params, camera, pose))
+        depth_m = expected_depth_m(render(params, camera, pose, near_m=near_m))
         valid_depth_m = depth_m[depth_m > 0]
         photo = Place(
             T_WC=pose, pivot_m=float(valid_depth_m.median()) if len(valid_depth_m) else radius_m

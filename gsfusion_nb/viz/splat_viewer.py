@@ -129,7 +129,11 @@ class SplatViewer(LiveOutput, anywidget.AnyWidget):
             self._read()
             start = keyframes[0].T_WC if T_WC is None and keyframes else T_WC
             places = places_of(
-                self._params[splat_rows.finite_rows(self._params)], self.camera, start, up_axis
+                self._params[splat_rows.finite_rows(self._params)],
+                self.camera,
+                start,
+                up_axis,
+                self._near_m,
             )
         super().__init__(
             colour_by=colour_by,

@@ -13,6 +13,7 @@ from gsfusion_nb.mapping.gps_slam import over_surface
 from gsfusion_nb.render.constants import NEAR_PLANE_M
 from gsfusion_nb.render.near_plane import LEAST_PLANE_M, near_plane_m
 from gsfusion_nb.types import Camera, Frame, GaussianParams
+from gsfusion_nb.viz import SplatViewer
 
 CAMERA = Camera(width=32, height=24, fx=30.0, fy=30.0, cx=16.0, cy=12.0)
 TSDF: dict[str, Any] = {
@@ -79,3 +80,12 @@ def test_gps_slam_draws_near_gaussians_over_its_surface():
     shown = dataclasses.replace(over_surface(mapper), params=near).render(CAMERA, torch.eye(4))
     bare = mapper.render(CAMERA, torch.eye(4))
     assert (shown.rgb - bare.rgb).abs().max() > 0.2
+
+
+def test_a_viewer_turns_around_what_is_near():
+    mapper = make_mapper(SETTINGS["gsfusion"])
+    for index in range(3):
+        mapper.step(wall(index, 0.15))
+    viewer = SplatViewer(mapper)
+    assert viewer.rules["near_m"] == 0.1
+    assert viewer.pivot_m == pytest.approx(0.15, abs=0.03)

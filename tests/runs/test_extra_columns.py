@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import math
 import shutil
 from typing import Any
 
@@ -99,6 +100,18 @@ def test_a_gaussian_that_no_frame_shows_has_zeros(map_of_three, frames):
     for column in columns.values():
         assert not column[1].any()
     assert columns["seen_px"][0] > 0
+
+
+def test_gaussians_before_the_near_plane_count_where_it_is_nearer(map_of_three, frames):
+    params = map_of_three.params
+    camera_W = frames[0].T_WC[:3, 3]
+    near = dataclasses.replace(
+        params,
+        xyz_W=camera_W + 0.05 * (params.xyz_W - camera_W),
+        log_scale=params.log_scale + math.log(0.05),
+    )
+    assert not extra_columns(near, frames[:1])["seen_px"].any()
+    assert (extra_columns(near, frames[:1], 0.01)["seen_px"] > 3).all()
 
 
 def test_frames_without_images_give_no_columns(map_of_three, frames):

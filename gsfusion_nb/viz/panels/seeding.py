@@ -247,4 +247,5 @@ def _render_seeds(ctx: SeedContext, seeds: Seeds, *, with_map: bool) -> Picture:
     model.append(dataclasses.replace(seeds, tag=seeds.tag.to(torch.int32)))
     if len(model) == 0:
         return np.zeros((ctx.camera.height, ctx.camera.width, 3), np.uint8)
-    return to_uint8(render(model.params, ctx.camera, ctx.frame.T_WC).rgb)
+    near_m = ctx.reading.near_plane_m
+    return to_uint8(render(model.params, ctx.camera, ctx.frame.T_WC, near_m=near_m).rgb)
